@@ -186,7 +186,9 @@ def gaussian_process(folder: Path, ids: Collection[str] = (), *, threads: int = 
     scene = look_at(folder, threads)
     reduced = scene.null.reduced(scene.residual)
     p = float(chi2.sf(reduced @ reduced, scene.n))
-    sizes = scene.white(generic_columns(scene.bench, float(scene.noise.marker_std.mean())))
+    bench = scene.bench
+    marker_std = float(scene.noise.marker_std.mean())
+    sizes = scene.white(generic_columns(bench.layout, bench.base, bench.extent, marker_std, bench.settings))
     gains = [fit_amplitudes(reduced, scene.null.reduced(columns))[0] for columns in sizes]
     patch = sizes[int(np.argmax(gains))]
     return {

@@ -95,7 +95,7 @@ def test_a_model_without_equilibrium_at_once_is_near_without_equilibria(of_two, 
     np.testing.assert_array_equal(near.jacobian, found.jacobian)
 
 
-def test_a_fit_is_not_given_up_before_its_own_jacobian_is_known(of_two):
+def test_a_fit_is_not_given_up_for_a_borrowed_jacobian_that_is_wrong(of_two):
     parts = [part(of_two, "poisson"), part(of_two, "latency")]
     first, found = fit(of_two, parts[:1]), fit(of_two, parts)
     # A Jacobian of the wrong sign leads nowhere, one of zeros promises nothing.
@@ -106,8 +106,8 @@ def test_a_fit_is_not_given_up_before_its_own_jacobian_is_known(of_two):
             again = fit(of_two, parts, near=wrong, least=least)
             assert abs(again.objective - found.objective) < 0.5
     # Nor is it in the end, if all iterations gain.
-    ended = fit(with_iterations(of_two, 1), parts, near=wrong)
-    exact = fit(with_iterations(of_two, 0), parts, start=ended.x, near=wrong).jacobian
+    ended = fit(with_settings(of_two, most_iterations=1), parts, near=wrong)
+    exact = fit(with_settings(of_two, most_iterations=0), parts, start=ended.x, near=wrong).jacobian
     np.testing.assert_allclose(ended.jacobian, exact, atol=1e-6 * np.abs(exact).max())
 
 
@@ -129,10 +129,10 @@ def test_a_jacobian_that_a_step_has_shown_to_be_right_suffices_to_give_up(of_two
     assert counts[1.0] >= counts[40.0] + 2
 
 
-def with_iterations(target, most):
-    """Return the same target with another number of iterations of its fits, at most."""
+def with_settings(target, **of_fits):
+    """Return the same target with other settings of its fits."""
     bench = copy(target.bench)
-    bench.settings = replace(DEFAULT, fit=replace(DEFAULT.fit, most_iterations=most))
+    bench.settings = replace(DEFAULT, fit=replace(DEFAULT.fit, **of_fits))
     return replace(target, bench=bench)
 
 
@@ -240,6 +240,22 @@ def test_a_fit_that_is_of_use_ends_as_it_would_without_a_limit(of_two):
     least = free.log_evidence - 0.1
     held, same = predictions_of(of_two, lambda: fit(of_two, parts, start=far, least=least))
     assert (same, held.log_evidence) == (calls, free.log_evidence)
+
+
+def test_a_long_step_is_judged_by_what_its_part_should_gain(of_two):
+    parts = [part(of_two, "poisson"), part(of_two, "latency")]
+    found = fit(of_two, parts)
+    # Several steps of the greatest length away, with rows that are right: each gains most of what its part predicts.
+    far = found.x + np.array([0.0, 0.0, 1.2 * found.deviation[2]])
+    near = Near(far[:2], found.jacobian[:2])
+    steps = with_settings(of_two, longest=0.4)
+    again, calls = predictions_of(
+        of_two, lambda: fit(steps, parts, start=far, near=near, least=found.log_evidence + 1.5)
+    )
+    assert again.log_evidence == pytest.approx(found.log_evidence, abs=0.5)
+    gone, fewer = predictions_of(of_two, lambda: fit(steps, parts, start=far, near=near, least=1e6))
+    assert gone.log_evidence < found.log_evidence - 10.0
+    assert fewer == 1 + 1 + 1 < calls
 
 
 def test_the_price_of_a_choice_counts_in_what_a_fit_must_reach(of_two):

@@ -191,7 +191,7 @@ def test_the_generic_rival_and_the_misfit_test_follow_their_numbers():
     def shapes(**evidence):
         bench = copy(target.bench)
         bench.settings = of_groups(evidence=evidence)
-        return generic_columns(bench, 0.01), smooth_subspaces(
+        return generic_columns(bench.layout, bench.base, bench.extent, 0.01, bench.settings), smooth_subspaces(
             bench.layout, bench.base, bench.extent, target.noise, bench.settings
         )
 

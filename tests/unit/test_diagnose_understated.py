@@ -107,7 +107,10 @@ def assumed(markers=1.0, forces=1.0, n_nuisances=0):
 
 def found_in(target, generic=None, rules=RULES):
     size = target.bench.layout.size
-    return larger_noise(target, fit(target, []), np.zeros((1, size)) if generic is None else generic, rules)
+    found, bench = fit(target, []), target.bench
+    more = np.zeros((1, size)) if generic is None else generic
+    rows = np.concatenate([target.null.nuisances, target.slopes(found), more])
+    return larger_noise(target.noise, bench.experiment, bench.layout, found.residual, rows, rules)
 
 
 @pytest.mark.parametrize("n_nuisances", [0, 150])

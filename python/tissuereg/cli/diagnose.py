@@ -87,7 +87,7 @@ def _outcome(answer: dict[str, Any], clock: Stopwatch, args: argparse.Namespace)
         if family is not None and family["alone"]:
             lines.append(f"    or another one of the {family['words']}: {family['reason']}")
     lines += [
-        f"  not stated: {one['id']} fits best, but its change differs by {one['differs_by']}, p = {one['p']:.1g}"
+        f"  not stated: {one['id']} fits, but its change differs by {one['differs_by']}, p = {one['p']:.1g}"
         for one in answer.get("constancy", ())
         if not one["holds"]
     ]

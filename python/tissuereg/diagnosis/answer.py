@@ -294,8 +294,8 @@ class BodyDiagnosis(Diagnosis):
     extended : Experiment
         The believed experiment with the findings as effects, and the fitted modulus where the data determine it.
     constancy : tuple of Constancy
-        For every cause that was found whether its change is the same in all parts of the data; where one is not, no
-        cause is stated.
+        For every cause that was found whether its change is the same in all parts of the data. Where that of the first
+        is not, no cause is stated; a later one is given up with those found after it, which stand last.
     outside : tuple of Outside
         Comparison of every cause that was found with effects outside the catalogue; where one of these is likelier, no
         cause is stated, or its family alone.

@@ -129,11 +129,17 @@ class Bench:
         return Tangents(self.predictor)
 
     def by(self, direction: "Callable[[State], Sequence[Cause]]", count: int) -> FloatArray:
-        """Return the derivatives of the prediction by `count` parameters (`Tangents.columns`)."""
+        """Return the derivatives (count, size) of the prediction by `count` parameters, mm and mN per unit of each.
+
+        `direction`: of an equilibrium, what one unit of each parameter moves (`Tangents.columns`).
+        """
         return self.tangents.columns(direction, count)
 
     def by_fields(self, shares: "sparse.csr_array") -> FloatArray:
-        """Return the derivatives of the prediction by the modulus in parts of the body (`Tangents.by_fields`)."""
+        """Return the derivatives (n_fields, size) of the prediction by the relative modulus in parts of the body.
+
+        `shares` (n_tets, n_fields): of each tetrahedron in each part; mm and mN for a doubled modulus.
+        """
         return self.tangents.by_fields(shares)
 
     @cached_property

@@ -208,18 +208,19 @@ def fit(
     for remaining in reversed(range(limits.most_iterations)):
         step = solver.step(x, slopes, reduced)
         # How much evidence is lacking.
-        excess = least - solver.log_evidence(objective, slopes, choices)
-        if exact and excess > limits.further_gains * solver.predicted_decrease(step, slopes):
+        excess, whole = least - solver.log_evidence(objective, slopes, choices), solver.predicted_decrease(step, slopes)
+        if exact and excess > limits.further_gains * whole:
             break
-        step *= min(1.0, limits.longest / max(float(np.abs(step / solver.deviation).max()), 1e-12))
-        gained, expected, was_exact = 0.0, solver.predicted_decrease(step, slopes), exact
-        for share in limits.shares if expected > limits.least_predicted else ():
+        cut = min(1.0, limits.longest / max(float(np.abs(step / solver.deviation).max()), 1e-12))
+        step *= cut
+        gained, expected, was_exact = 0.0, cut * (2.0 - cut) * whole, exact
+        for share in limits.shares if cut * cut * whole > limits.least_predicted else ():
             trial = solver.predict(x + share * step)
             if trial is None:
                 continue
             value, rest = solver.objective(x + share * step, trial)
             if value < objective:
-                gained = objective - value
+                gained, expected = objective - value, share * cut * (2.0 - share * cut) * whole
                 jacobian = solver.updated(jacobian, share * step, trial - prediction)
                 exact = False
                 x, prediction, objective, reduced = x + share * step, trial, value, rest
@@ -232,7 +233,7 @@ def fit(
         right = was_exact or abs(gained - expected) <= limits.as_expected * max(expected, limits.least_gain)
         shown = shown or (right and gained >= limits.least_gain)
         # What a Jacobian that is in part that of the similar model may hide, once a step has shown that it is right.
-        hidden = 0.0 if own else limits.borrowed + expected if shown else np.inf
+        hidden = 0.0 if own else limits.borrowed + whole if shown else np.inf
         if gained < limits.least_gain:
             if exact or excess > hidden:
                 break

@@ -15,7 +15,7 @@ markers that slip or are exchanged do not count as noise.
 """
 
 from dataclasses import asdict, dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy.stats import chi2
@@ -25,9 +25,6 @@ from tissuereg.diagnosis.settings import DEFAULT, NoiseSettings
 from tissuereg.diagnosis.signals import CasePart, SignalLayout, orthonormal
 from tissuereg.errors import NoiseError
 from tissuereg.experiment.experiment import Experiment
-
-if TYPE_CHECKING:
-    from tissuereg.diagnosis.fit import Fit, FitTarget
 
 #: Verdict of data that are consistent with the model, but not with the stated noise.
 UNDERSTATED = "understated-noise"
@@ -258,16 +255,22 @@ class UnderstatedNoise:
         return {**asdict(self), "unit": self.unit, "sentence": self.sentence}
 
 
-def larger_noise(target: "FitTarget", left: "Fit", generic: FloatArray, settings: NoiseSettings) -> Noise | None:
-    """Return the noise that explains what a fit leaves where it is larger than that of the target; None where not.
+def larger_noise(
+    noise: Noise,
+    experiment: Experiment,
+    layout: SignalLayout,
+    left: FloatArray,
+    rows: FloatArray,
+    settings: NoiseSettings,
+) -> Noise | None:
+    """Return the noise that explains what a fit leaves where it is larger than the assumed `noise`; None where not.
 
-    `left`: the best fit; `generic` (p, size): whitened columns of the generic rival.
+    `left` (size,): residual of the best fit; `rows` (k, size): all that may change the data beside noise; both whitened
+    by the assumed noise.
     """
-    layout, noise = target.bench.layout, target.noise
-    rows = np.concatenate([target.null.nuisances, target.slopes(left), generic])
-    of_markers, of_forces = _channels(rows, left.residual, layout, settings)
+    of_markers, of_forces = _channels(rows, left, layout, settings)
     # Rest frames may already have shown a part of what is not stated.
-    before = float(np.median(noise.marker_std)) / target.bench.experiment.marker_std
+    before = float(np.median(noise.marker_std)) / experiment.marker_std
     by_markers, evidence = _larger(of_markers, settings, before) or (1.0, noise.evidence)
     by_forces, force_evidence = _larger(of_forces, settings) or (1.0, noise.force_evidence)
     if by_markers == by_forces == 1.0:

@@ -181,7 +181,7 @@ def _judged(bank: Bank, believed: "BelievedModel", outside: Callable[[], Bank], 
     """Return the causes found under the noise of a believed model; other arguments as for `_searched`."""
     target, null, noise = believed.target, believed.null, believed.target.noise
     bench, layout, settings = target.bench, target.bench.layout, target.bench.settings
-    generic = generic_columns(bench, float(noise.marker_std.mean()))
+    generic = generic_columns(layout, bench.base, bench.extent, float(noise.marker_std.mean()), settings)
     bench.progress("screening")
     screen = Screen(bank, generic, noise, layout, target.correction, null)
     nulls = draw_nulls(screen, null, noise, layout, list(believed.mesh_errors), seed, settings)
@@ -219,19 +219,20 @@ def _constant(
 ) -> tuple[Search, list[FittedPart], list[Constancy], list[Constancy]]:
     """Return the search, its fitted causes, and the constancy tests of these and of causes given up.
 
-    A cause that is not constant is given up with those found after it, and the search ends before it; the first one is
-    kept for the verdict.
+    A cause that is not constant is given up with those found after it: the search is repeated, and ends before its
+    round. One of the first round is kept for the verdict.
     """
     target, rules = believed.target, believed.target.bench.settings.constancy
     most, given_up = target.bench.settings.search.most_causes, list[Constancy]()
     while True:
         found = search(target, screen, nulls.thresholds, most)
         parts = fitted_parts(found.target or target, found.final, believed.null, nulls.residuals, seed, rules)
-        tested = [(part.number, one) for part in parts if (one := part.constancy(rules.level)) is not None]
-        failed = [(number, one) for number, one in tested if not one.holds]
-        if not failed or failed[0][0] == 0:
+        rounds = list(found.rounds())
+        tested = [(rounds[part.number], one) for part in parts if (one := part.constancy(rules.level)) is not None]
+        first = min((number for number, one in tested if not one.holds), default=0)
+        if first == 0:
             return found, parts, [one for _, one in tested], given_up
-        most, given_up = failed[0][0], [*(one for _, one in failed), *given_up]
+        most, given_up = first, [*(one for number, one in tested if number >= first), *given_up]
 
 
 def _beside(finding: Finding, outside: Outside) -> Finding:
@@ -251,8 +252,9 @@ def _with_larger_noise(
     bank: Bank, believed: "BelievedModel", first: _Judged, outside: Callable[[], Bank], *, silent: bool, seed: int
 ) -> "tuple[BelievedModel, _Judged] | None":
     """Return model and answer under larger noise where that alone explains what the best fit leaves, else None."""
-    bench, generic = believed.target.bench, first.screen.generic_white[-1]
-    noise = larger_noise(believed.target, first.best, generic, bench.settings.noise)
+    target, best, bench = believed.target, first.best, believed.target.bench
+    rows = np.concatenate([target.null.nuisances, target.slopes(best), first.screen.generic_white[-1]])
+    noise = larger_noise(target.noise, bench.experiment, bench.layout, best.residual, rows, bench.settings.noise)
     if noise is None:
         return None
     bench.progress("noise larger than stated")

@@ -8,19 +8,16 @@ the actuator had jammed. Its size is unknown: the evidence is the mean over seve
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
 from tissuereg._base.arrays import BoolArray, FloatArray
-from tissuereg.diagnosis.settings import DEFAULT, NuisanceSettings, OutsideSettings, ShapeSettings
+from tissuereg.diagnosis.settings import DEFAULT, DiagnoseSettings, NuisanceSettings, OutsideSettings, ShapeSettings
 from tissuereg.errors import ExperimentError
 from tissuereg.experiment.experiment import Experiment
-
-if TYPE_CHECKING:
-    from tissuereg.diagnosis.bench import Bench
 
 _T = TypeVar("_T", bound=np.generic)
 
@@ -220,14 +217,16 @@ def orthonormal(columns: FloatArray) -> FloatArray:
     return np.asarray(rows[sizes > _LEAST * sizes[0]])
 
 
-def generic_columns(bench: "Bench", marker_std: float) -> FloatArray:
+def generic_columns(
+    layout: SignalLayout, base: FloatArray, extent: float, marker_std: float, settings: DiagnoseSettings = DEFAULT
+) -> FloatArray:
     """Return the changes that the generic rival, smooth and without a physical cause, makes, for several sizes of it.
 
-    `marker_std`: typical noise of a coordinate, mm. Result: (n_sizes, p, size), changes of all measured numbers by one
+    `base` (size,): prediction of the believed model, mm and mN; `extent`: of the body, mm; `marker_std`: typical noise
+    of a coordinate, mm. Result: (n_sizes, p, size), changes of all measured numbers by one
     prior standard deviation of each of the rival's p amplitudes, mm and mN.
     """
-    layout, base, rules = bench.layout, bench.base, bench.settings.evidence
-    patterns = smooth_patterns(layout.reference, bench.extent, bench.settings.nuisances)
+    rules, patterns = settings.evidence, smooth_patterns(layout.reference, extent, settings.nuisances)
     markers: list[FloatArray] = []
     forces: list[FloatArray] = []
     jams: list[FloatArray] = []

@@ -242,8 +242,8 @@ impl Common {
         if let Some((place, fraction)) = self.layout.set.zip(self.set) {
             let strain = log_strain_beyond(row[place].sqrt(), &self.without_swelling(h));
             if let Some((values, axes)) = strain {
-                let square = values.iter().map(|value| value * value).sum();
-                if square > row[place] {
+                let square: f64 = values.iter().map(|value| value * value).sum();
+                if square > row[place] && square.is_finite() {
                     row[place] = square;
                     let back = values.map(|value| (-fraction * value).exp());
                     set_matrix(row, place + 1, &spectral(&back, &axes));

@@ -125,13 +125,20 @@ class Cause(ABC):
     constant: ClassVar[bool] = True
     absolute: ClassVar[bool] = False
 
-    def __init_subclass__(cls, **stated: str | bool | tuple[str, ...]) -> None:
+    def __init_subclass__(
+        cls,
+        *,
+        id: str | None = None,
+        family: str | None = None,
+        discrete: tuple[str, ...] | None = None,
+        constant: bool | None = None,
+        absolute: bool | None = None,
+    ) -> None:
         """Keep what a cause states; refuse one without a family, which a diagnosis would miss when it names it."""
+        stated = {"id": id, "family": family, "discrete": discrete, "constant": constant, "absolute": absolute}
         for key, value in stated.items():
-            if key not in Cause.__annotations__:
-                message = f"a cause states no `{key}`"
-                raise TypeError(message)
-            setattr(cls, key, value)
+            if value is not None:
+                setattr(cls, key, value)
         if "id" in vars(cls) and not hasattr(cls, "family"):
             message = f"the cause '{cls.id}' must state its `family`"
             raise TypeError(message)

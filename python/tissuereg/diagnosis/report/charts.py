@@ -76,7 +76,7 @@ def possible_words(one: Mapping[str, Any]) -> str:
 def inconstant_words(one: Mapping[str, Any]) -> str:
     """Return a cause whose change differs from part to part of the data as a sentence, plain text."""
     return (
-        f"Not stated: {plain_name(one['id'])}. It fits best, but its change differs by {one['differs_by']} (p = "
+        f"Not stated: {plain_name(one['id'])}. It fits, but its change differs by {one['differs_by']} (p = "
         f"{one['p']:.1g}), as that of the true cause would not: look for one that the catalogue lacks."
     )
 
