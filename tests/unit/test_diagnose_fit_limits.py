@@ -105,6 +105,11 @@ def test_a_fit_is_not_given_up_for_a_borrowed_jacobian_that_is_wrong(of_two):
         for least in (-np.inf, found.log_evidence - 1.0):
             again = fit(of_two, parts, near=wrong, least=least)
             assert abs(again.objective - found.objective) < 0.5
+    alone = fit(of_two, parts[:1])
+    # Where no row promises a gain, nothing has shown that they are right.
+    still, least = Near(alone.mean, 0.0 * alone.jacobian), alone.log_evidence - 1.0
+    _, calls = predictions_of(of_two, lambda: fit(of_two, parts[:1], near=still, least=least))
+    assert calls > 1
     # Nor is it in the end, if all iterations gain.
     ended = fit(with_settings(of_two, most_iterations=1), parts, near=wrong)
     exact = fit(with_settings(of_two, most_iterations=0), parts, start=ended.x, near=wrong).jacobian
@@ -127,6 +132,11 @@ def test_a_jacobian_that_a_step_has_shown_to_be_right_suffices_to_give_up(of_two
     # By little, within what the known rows may hide, all rows are evaluated in the end; by much they are not.
     assert counts[40.0] == 1 + 1 + 1
     assert counts[1.0] >= counts[40.0] + 2
+    # A large gain could go on; it is given up once the next step gains nothing.
+    far = found.x + np.array([0.0, 0.0, 9.0 * np.sqrt(found.covariance[2, 2])])
+    near, least = Near(far[:2], found.jacobian[:2]), found.log_evidence + 20.0
+    _, calls = predictions_of(of_two, lambda: fit(of_two, parts, near=near, start=far, least=least))
+    assert calls <= counts[40.0] + 1
 
 
 def with_settings(target, **of_fits):
