@@ -149,7 +149,7 @@ def test_a_cause_that_a_later_one_makes_redundant_is_removed(of_two, monkeypatch
         return replace(step, candidates=[candidate], found=candidate, proof=None, figures=None)
 
     monkeypatch.setattr(search_module._Bodies, "round", misled)
-    found = search(target, screen, {"latency": 6.0, "poisson": 6.0})
+    found = search(target, screen, {"latency": 6.0, "poisson": 6.0}, 3)
     assert found.final.ids == ("latency",)
     assert [step.found.id for step in found.steps if step.found is not None] == ["latency"]
     assert base.parts == ()
