@@ -30,7 +30,7 @@ from tissuereg.diagnosis.fit import Fit, FitTarget, predicted
 from tissuereg.diagnosis.nuisances import effect_nuisances
 from tissuereg.diagnosis.screen import Screen
 from tissuereg.diagnosis.settings import DEFAULT, ConstancySettings
-from tissuereg.diagnosis.signals import CasePart, SignalLayout, load_history
+from tissuereg.diagnosis.signals import CasePart, SignalLayout, load_history, spanning
 from tissuereg.experiment.experiment import Case, Experiment
 
 #: Families by id, in words.
@@ -43,9 +43,6 @@ FAMILIES = {
     "actuator": "errors of actuators",
     "tracker": "errors of the tracker",
 }
-
-#: Singular values below this share of the largest are taken for zero.
-_LEAST = 1e-6
 
 
 @dataclass(frozen=True)
@@ -86,7 +83,7 @@ class AfterFit:
     @classmethod
     def of(cls, residual: FloatArray, draws: FloatArray, slopes: FloatArray) -> "AfterFit":
         """Return what is left of a residual and of draws, given the changes (k, size) by the parameters."""
-        own = _orthonormal(slopes, _LEAST)
+        own = spanning(slopes)
         return cls(_beside(residual, own), _beside(draws, own), own)
 
     def inconstancies(
@@ -124,7 +121,7 @@ class AfterFit:
         lengths = np.linalg.norm(kept, axis=1, keepdims=True)
         if not (lengths > least).any():
             return None
-        basis = _orthonormal((kept / np.maximum(lengths, 1e-300))[lengths[:, 0] > least], settings.least_direction)
+        basis = spanning((kept / np.maximum(lengths, 1e-300))[lengths[:, 0] > least], settings.least_direction)
         power, sizes = ((self._scaled @ basis.T) ** 2).sum(axis=1)[:, None], np.square(settings.sizes)
         return log_mean_exp(0.5 * power * sizes / (1.0 + sizes) - 0.5 * len(basis) * np.log1p(sizes), axis=1)
 
@@ -347,12 +344,6 @@ def phases(case: Case, part: CasePart, least: float) -> dict[str, FloatArray]:
         "after": ~inside & (frame > on[-1] if len(on) else False),
     }
     return {name: np.asarray(frames, np.float64) for name, frames in found.items() if frames.any()}
-
-
-def _orthonormal(rows: FloatArray, least: float) -> FloatArray:
-    """Return orthonormal rows (m, size) that span rows (k, size), without singular values below a share `least`."""
-    _, sizes, basis = np.linalg.svd(rows, full_matrices=False)
-    return np.asarray(basis[sizes > least * sizes[0]])
 
 
 def _beside(rows: FloatArray, own: FloatArray) -> FloatArray:

@@ -213,14 +213,14 @@ def fit(
             break
         cut = min(1.0, limits.longest / max(float(np.abs(step / solver.deviation).max()), 1e-12))
         step *= cut
-        gained, expected, was_exact = 0.0, cut * (2.0 - cut) * whole, exact
+        gained, taken, was_exact = 0.0, cut, exact
         for share in limits.shares if cut * cut * whole > limits.least_predicted else ():
             trial = solver.predict(x + share * step)
             if trial is None:
                 continue
             value, rest = solver.objective(x + share * step, trial)
             if value < objective:
-                gained, expected = objective - value, share * cut * (2.0 - share * cut) * whole
+                gained, taken = objective - value, share * cut
                 jacobian = solver.updated(jacobian, share * step, trial - prediction)
                 exact = False
                 x, prediction, objective, reduced = x + share * step, trial, value, rest
@@ -230,6 +230,7 @@ def fit(
                 # A shorter step would hardly decrease it further.
                 break
         excess -= gained
+        expected = taken * (2.0 - taken) * whole
         right = was_exact or abs(gained - expected) <= limits.as_expected * max(expected, limits.least_gain)
         shown = shown or (right and gained >= limits.least_gain)
         # What a Jacobian that is in part that of the similar model may hide, once a step has shown that it is right.

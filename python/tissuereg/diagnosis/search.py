@@ -10,7 +10,7 @@ distance from that, in the logarithm of the modulus and in prior standard deviat
 held-out data better than the believed value and the generic rival.
 """
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from copy import copy
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
@@ -130,6 +130,11 @@ class Step:
         return replace(self, found=top, shift=self.shift + top.gain - self.lead - self.found.gain, lead=0.0)
 
 
+def _rounds(steps: Sequence[Step]) -> dict[int, tuple[Step, Candidate]]:
+    """Return the rounds that accepted a cause, in order and by number, each with the cause."""
+    return {i: (step, step.found) for i, step in enumerate(steps) if step.found is not None}
+
+
 @dataclass(frozen=True, eq=False)
 class Search:
     """All rounds of the search for causes.
@@ -147,7 +152,7 @@ class Search:
 
     def rounds(self) -> dict[int, tuple[Step, Candidate]]:
         """Return the rounds that accepted a cause, in order and by number, each with the cause."""
-        return {i: (step, step.found) for i, step in enumerate(self.steps) if step.found is not None}
+        return _rounds(self.steps)
 
     def withdrawn(self, target: FitTarget) -> "Search":
         """Return the same rounds with all findings withdrawn, so that the final model is the believed one."""
@@ -194,7 +199,7 @@ class _FoundCauses:
 
     def rounds(self) -> list[int]:
         """Return the numbers of the rounds of the causes, in their order."""
-        return [number for number, step in enumerate(self.steps) if step.found is not None]
+        return list(_rounds(self.steps))
 
     def with_steps(self, changed: Mapping[int, Step]) -> tuple[Step, ...]:
         """Return all rounds, of which some are changed, by number."""

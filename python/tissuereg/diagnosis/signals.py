@@ -213,8 +213,16 @@ def orthonormal(columns: FloatArray) -> FloatArray:
     columns = columns[lengths > 0.0] / lengths[lengths > 0.0, None]
     if not len(columns):
         return columns
-    _, sizes, rows = np.linalg.svd(columns, full_matrices=False)
-    return np.asarray(rows[sizes > _LEAST * sizes[0]])
+    return spanning(columns)
+
+
+def spanning(rows: FloatArray, least: float = _LEAST) -> FloatArray:
+    """Return orthonormal rows (m, size) that span rows (k, size), without singular values below a share of the largest.
+
+    `least`: that share; k is not 0.
+    """
+    _, sizes, basis = np.linalg.svd(rows, full_matrices=False)
+    return np.asarray(basis[sizes > least * sizes[0]])
 
 
 def generic_columns(
@@ -223,8 +231,8 @@ def generic_columns(
     """Return the changes that the generic rival, smooth and without a physical cause, makes, for several sizes of it.
 
     `base` (size,): prediction of the believed model, mm and mN; `extent`: of the body, mm; `marker_std`: typical noise
-    of a coordinate, mm. Result: (n_sizes, p, size), changes of all measured numbers by one
-    prior standard deviation of each of the rival's p amplitudes, mm and mN.
+    of a coordinate, mm. Result: (n_sizes, p, size), changes of all measured numbers by one prior standard deviation of
+    each of the rival's p amplitudes, mm and mN.
     """
     rules, patterns = settings.evidence, smooth_patterns(layout.reference, extent, settings.nuisances)
     markers: list[FloatArray] = []

@@ -198,8 +198,8 @@ def proved(found: "BodyDiagnosis") -> str:
 
 def proofs_of(found: "BodyDiagnosis") -> dict[int, "HeldOut"]:
     """Return the held-out predictions of every finding by its number; a finding of the modulus has none."""
-    figures = {} if found.details is None else {i: step.figures for i, step in enumerate(found.details.search.steps)}
-    return {finding: held for number, finding in _stated(found).items() if (held := figures[number]) is not None}
+    steps = [] if found.details is None else found.details.search.steps
+    return {finding: held for number, finding in _stated(found).items() if (held := steps[number].figures) is not None}
 
 
 def _stated(found: "BodyDiagnosis") -> dict[int, int]:
